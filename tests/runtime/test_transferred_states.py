@@ -32,7 +32,7 @@ def test_before_a_reload_it_is_the_file(store, file):
     assert list(store.load()) == file.load()
 
 
-def test_what_is_handed_over_replaces_what_is_stored_but_for_other_valves(store, file):
+def test_transferred_states_replace_stored_ones_but_for_other_valves(store, file):
     file.save(
         [state("V1", "old"), state("V2", "removed before"), state("Service", "", POSITION[1])]
     )
@@ -51,9 +51,9 @@ def test_what_a_full_disk_refused_is_part_of_the_next_save(store, file):
     file.refuses = False
     store.save([state("V1", "at last")])
     assert texts(file.load()) == {"V1": "at last", "V2": "removed now"}
-    file.save([state("V2", "by somebody else")])
+    file.save([state("V2", "by another process")])
     store.save([])
-    assert texts(file.load())["V2"] == "by somebody else"
+    assert texts(file.load())["V2"] == "by another process"
 
 
 def test_what_is_set_aside_is_not_saved_again(store, file):
@@ -76,7 +76,7 @@ def test_a_file_that_cannot_be_read_ends_no_reload(store, file, monkeypatch):
     assert texts(store.load()) == {"V1": "new"}
 
 
-def test_damage_of_what_was_handed_over_is_no_news(store, file):
+def test_damage_of_a_transferred_state_is_not_reported(store, file):
     file.damaged = ("V1.RLS", "V2.RLS")
     store.transfer([state("V1", "new")], saved=True)
     assert store.damaged == ["V2.RLS"]

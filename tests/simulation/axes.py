@@ -25,6 +25,7 @@ from valvemap.pipeline.axis_states import checkpoints_of
 from valvemap.pipeline.kept_axes import LEARNT
 from valvemap.runtime.axes import LiveAxes
 from valvemap.runtime.sources import Part, Sources
+from valvemap.runtime.transferred_states import transfer
 from valvemap.vocabulary.signals import PER_VALVE, Signal
 
 LINES = (0, 1)
@@ -62,7 +63,7 @@ class Axes:
         self.delivers = False  # whether its source did, until an orderly stop
         self.installed, self.edits = InstalledAxis(), list(world.case.axis_edits)
         self.parts = [(0, self.installed)]  # how many were learnt before each configuration
-        self.given_up = {}  # by what it was valid under: its states, and what was learnt of it
+        self.given_up = {}  # by the terms of a map: its states, and the samples learnt
         first = first_state(self.installed.plan, self.case.period_s)
         (one,) = checkpoints_of(Axis(self.installed.plan), 0, {LEARNT: first})
         self.states.committed = self.states.durable = {(one.valve, one.estimator): one}
@@ -121,8 +122,7 @@ class Axes:
 
     async def transfer(self):
         """The configuration has ended: the next one has all states."""
-        states = self.live.keeper.states()
-        self.transferred.transfer(states, saved=await self.live.finish())
+        await transfer(self.live.keeper, self.live.finish, self.transferred)
 
     def edit(self):
         """Edit the configuration as drawn, between two lives."""

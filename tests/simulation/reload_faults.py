@@ -1,4 +1,4 @@
-"""Faults planted where one configuration hands over to another."""
+"""Faults planted in a reload of the configuration."""
 
 from unittest import mock
 

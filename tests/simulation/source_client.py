@@ -68,7 +68,7 @@ class Client:
         return json.dumps(mark).encode()
 
     def resume_at(self, position):
-        if self._has_inherited:  # more than what is stored
+        if self._has_inherited:  # a later position than the stored one
             return True
         self._subscription, self._message, self._known, self.started = json.loads(position)
         self.resumes_behind = self.server.sent_up_to(self._subscription, self._message)

@@ -27,19 +27,10 @@ WHERE = (
     *(15, 49, 452, 29, 2, 10, 55, 326, 1, 1, 133, 332),
 )
 FIRST = dict(zip(FAULTS, WHERE, strict=True))
+ENDS = "kill", "power", "stop", "reload"
 HAPPENING = (
-    *(
-        "kill",
-        "power",
-        "stop",
-        "reload",
-        "lost",
-        "axis lost",
-        "calls",
-        "rivals refused",
-        "rows read",
-    ),
-    *("led by a client", "commands"),
+    *("lost", "axis lost", "calls", "rivals refused", "rows read", "led by a client", "commands"),
+    *ENDS,
 )
 
 simulated = lru_cache(simulate)

@@ -24,7 +24,7 @@ from simulation.meeting import give_one_flow
 from simulation.overtaken import Overtaken
 from simulation.plant_server import Server
 from simulation.ports import give_signals
-from simulation.reloads import transfer
+from simulation.reloads import reload
 from simulation.shown import Shown
 from simulation.source_client import Client
 from simulation.stores import PastFile, RealPastFile, StateFile
@@ -271,7 +271,7 @@ class World:
             await taking.wait()
         at_work.cancel()
         if kind == "reload":
-            await transfer(self, live, sources, stop, supervising)
+            await reload(self, live, sources, stop, supervising)
         if kind != "stop":
             return
         judge.of_calm(self, [p.source for p in sources.parts])

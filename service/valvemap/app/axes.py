@@ -27,7 +27,7 @@ from valvemap.pipeline.store_ports import CheckpointStore, KeptElsewhere, Piece
 from valvemap.runtime.axes import AxisTap, LiveAxes
 from valvemap.runtime.sources import Sources, supervise_all
 from valvemap.runtime.supervisor import SupervisorSettings
-from valvemap.runtime.transferred_states import TransferredStates
+from valvemap.runtime.transferred_states import TransferredStates, transfer
 
 log = structlog.get_logger(__name__)
 
@@ -76,7 +76,7 @@ async def run_axes(
     try:
         await supervise_all(sources, live, clock, stop, supervision)
     finally:
-        store.transfer(live.keeper.states(), saved=await live.finish())
+        await transfer(live.keeper, live.finish, store)
 
 
 def build_live_axes(

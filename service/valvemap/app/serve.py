@@ -32,7 +32,7 @@ from valvemap.app.staged_start import complete, first_identification
 from valvemap.clock import SystemClock
 from valvemap.config.models import Config
 from valvemap.daemon_thread import unless_stopped
-from valvemap.errors import StorageError, ValvemapError
+from valvemap.errors import ValvemapError
 from valvemap.model.kernels import interpreted
 from valvemap.model.kernels.warmed_up import was_warmed_up
 from valvemap.model.samples import Samples
@@ -42,7 +42,7 @@ from valvemap.runtime.dynamics import LiveDynamics
 from valvemap.runtime.live import LiveService
 from valvemap.runtime.past import PastKeeper
 from valvemap.runtime.sources import supervise_all
-from valvemap.runtime.transferred_states import TransferredStates
+from valvemap.runtime.transferred_states import TransferredStates, transfer
 from valvemap.storage.checkpoints import CheckpointFile
 from valvemap.storage.history import HistoryFile
 
@@ -243,17 +243,8 @@ async def _live(
         await completing  # raises if the kernels could not be compiled
     if not goes_on:
         return None
-    await _transfer(live, stores.of_valves)
+    await transfer(live.keeper, live.keep, stores.of_valves)
     return following.result()
-
-
-async def _transfer(live: LiveService, store: TransferredStates) -> None:
-    states, saved = live.keeper.states(), False
-    try:
-        saved = await live.keep()
-    except StorageError as error:
-        log.warning("checkpoint not saved, its states are transferred", reason=str(error))
-    store.transfer(states, saved=saved)
 
 
 async def _together(ended: asyncio.Event, *lives: Coroutine[Any, Any, None]) -> None:

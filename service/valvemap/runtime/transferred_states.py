@@ -1,10 +1,15 @@
 """The checkpoint store over reloads: one configuration's states are transferred to the next."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Awaitable, Callable, Mapping, Sequence
+
+import structlog
 
 from valvemap.errors import StorageError
 from valvemap.pipeline.store_ports import Checkpoint, CheckpointStore
 from valvemap.runtime.kept_position import POSITION
+from valvemap.runtime.state_keeper import StateKeeper
+
+log = structlog.get_logger(__name__)
 
 _Name = tuple[str, str]
 
@@ -69,6 +74,21 @@ class TransferredStates:
         """``<Valve>.<Estimator>`` whose newest state was damaged, unless it was transferred."""
         transferred = {".".join(name) for name in self._transferred or ()}
         return [name for name in self._store.damaged if name not in transferred]
+
+
+async def transfer(
+    keeper: StateKeeper, keep: Callable[[], Awaitable[bool]], store: TransferredStates
+) -> None:
+    """Save the states of a configuration that ends, and transfer them, saved or not.
+
+    ``keep`` saves them, and returns whether all were saved.
+    """
+    states, saved = keeper.states(), False
+    try:
+        saved = await keep()
+    except StorageError as error:
+        log.warning("checkpoint not saved, its states are transferred", reason=str(error))
+    store.transfer(states, saved=saved)
 
 
 def _name(one: Checkpoint) -> _Name:
